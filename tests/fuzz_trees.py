@@ -28,8 +28,8 @@ from lodbench.datasets.folder import ABOUT_FILE, FolderParams, open_folder
 from lodbench.datasets.pose_files import read_pose_file
 from lodbench.errors import LodbenchError
 from lodbench.geometry import Pose
-from lodbench.harness.remote import packed, unpacked
 from lodbench.harness.remote.method import RemoteMethod, RunnerParams
+from lodbench.harness.remote.process import packed, unpacked
 from lodbench.methods.protocol import Estimate
 from lodbench.segmentation.polygon_files import FORMATS, read_polygons
 from tests import fuzz_readers

@@ -16,8 +16,8 @@ from lodbench.errors import ConfigError, DatasetError
 from lodbench.geometry import Camera, Pose
 from lodbench.harness.conformance.methods import right_name
 from lodbench.harness.conformance.trial import Violation
-from lodbench.harness.remote import MalformedMessage
 from lodbench.harness.remote.method import About
+from lodbench.harness.remote.process import MalformedMessage
 from lodbench.methods.registry import ConfiguredMethod
 from lodbench.photos.camera import camera_from_photo
 from lodbench.photos.metadata import PhotoMetadata

@@ -88,7 +88,10 @@ COMMANDS = {
         "lodbench.cli.doctor:main_plugin",
         "check any other plug-in likewise: see docs/plugins.md",
     ),
-    "completion": ("lodbench.cli:main_completion", "print a script that completes commands in bash or zsh"),
+    "completion": (
+        "lodbench.cli.shell:main_completion",
+        "print a script that completes commands in bash or zsh",
+    ),
 }
 
 # Action of `lodbench dataset` -> (as of ``COMMANDS``; the words begin with the action; one line of help).

@@ -30,8 +30,8 @@ from lodbench.execution.executor import ExecutorParams
 from lodbench.findings import FAULT, OK, Check
 from lodbench.harness import Run, RunSettings, run_method
 from lodbench.harness.city import open_city
-from lodbench.harness.remote import RunnerFault
 from lodbench.harness.remote.method import INPROCESS, SUBPROCESS, RemoteMethod, RunnerParams
+from lodbench.harness.remote.process import RunnerFault
 from lodbench.harness.runs import artefacts, gallery, requirements
 from lodbench.harness.runs.basin import Basin, BasinStep, CostGrid, basin_steps, protocol_lines, write_basin
 from lodbench.harness.runs.run import required_queries

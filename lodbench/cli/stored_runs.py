@@ -15,7 +15,7 @@ from lodbench.cli.parser import Parser, report_fault
 from lodbench.cli.verify import DataOptions, read_config, reopen_dataset, run_folders, verify_folder
 from lodbench.datasets.query import Dataset
 from lodbench.errors import ConfigError, DatasetError, LodbenchError
-from lodbench.execution import format_seconds
+from lodbench.execution.progress import format_seconds
 from lodbench.harness.city import open_city
 from lodbench.harness.export import (
     CITY,

@@ -9,9 +9,9 @@ from pathlib import Path
 
 import pytest
 
-from lodbench.cli import main, usage
 from lodbench.cli.parser import COMMANDS, Parser, load_command, waiting
 from lodbench.cli.settings import SETTINGS_COMMANDS, config_text, groups_of, settings_in, settings_of_group
+from lodbench.cli.shell import main, usage
 from lodbench.errors import ConfigError
 from lodbench.plugins import config_files
 from tests.citymodel.gml_text import box_city

@@ -6,7 +6,7 @@ import re
 
 import pytest
 
-from lodbench.execution import Ledger, Progress, ProgressCallback, format_seconds
+from lodbench.execution.progress import Ledger, Progress, ProgressCallback, format_seconds
 from lodbench.storage.disk import Disk, another_disk
 
 
@@ -25,7 +25,7 @@ class TestProgress:
     def test_long_work_leaves_a_line_now_and_then(self, monkeypatch):
         log = io.StringIO()
         clock = iter([0.0, 59.0, 61.0, 90.0, 122.0])  # the first item compiles
-        monkeypatch.setattr("lodbench.execution.time.monotonic", lambda: next(clock))
+        monkeypatch.setattr("lodbench.execution.progress.time.monotonic", lambda: next(clock))
         with Progress("views", 8, log) as progress:
             for _ in range(4):
                 progress.advance()
@@ -42,7 +42,7 @@ class TestProgress:
         screen = Terminal()
         # A first item of a minute, then four a second.
         clock = iter([0.0, *(60 + step / 4 for step in range(60))])
-        monkeypatch.setattr("lodbench.execution.time.monotonic", lambda: next(clock))
+        monkeypatch.setattr("lodbench.execution.progress.time.monotonic", lambda: next(clock))
         with Progress("views", 1000, screen) as progress:
             for _ in range(3):
                 progress.advance()
@@ -56,7 +56,7 @@ class TestProgress:
     def test_what_was_there_already_is_no_pace(self, monkeypatch):
         log = io.StringIO()
         clock = iter([0.0, 190.0, 255.0])
-        monkeypatch.setattr("lodbench.execution.time.monotonic", lambda: next(clock))
+        monkeypatch.setattr("lodbench.execution.progress.time.monotonic", lambda: next(clock))
         with Progress("queries", 40, log, done=10) as progress:
             progress.advance()
             progress.advance()
@@ -65,7 +65,7 @@ class TestProgress:
     def test_an_unknown_total_is_not_made_up(self, monkeypatch):
         log = io.StringIO()
         clock = iter([0.0, 61.0])
-        monkeypatch.setattr("lodbench.execution.time.monotonic", lambda: next(clock))
+        monkeypatch.setattr("lodbench.execution.progress.time.monotonic", lambda: next(clock))
         with Progress("city.zip", None, log, "MB") as progress:
             progress.advance(45)
         assert log.getvalue() == "city.zip: 45 MB\n"

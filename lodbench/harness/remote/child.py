@@ -25,7 +25,7 @@ from lodbench.datasets.query import Query, Reference
 from lodbench.errors import LodbenchError
 from lodbench.execution.processes import single_threaded_blas
 from lodbench.geometry import Camera, Pose
-from lodbench.harness import remote
+from lodbench.harness.remote import process
 from lodbench.harness.runs.inputs import code_digest, words_in
 from lodbench.methods import protocol
 from lodbench.methods.localize import weight_files
@@ -46,7 +46,7 @@ class Pipe:
 
     def send(self, message: dict[str, Any]) -> None:
         """Sends a message, with the number of the one it answers."""
-        self._target.write(remote.packed({"number": self._number, **message}))
+        self._target.write(process.packed({"number": self._number, **message}))
         self._target.flush()
 
     def receive(self) -> dict[str, Any]:
@@ -63,8 +63,8 @@ class Pipe:
 
         self._number += 1
         try:
-            return remote.numbered(remote.unpacked(read), self._number)
-        except remote.MalformedMessage as error:
+            return process.numbered(process.unpacked(read), self._number)
+        except process.MalformedMessage as error:
             raise SystemExit(error.message) from error
 
     def ask(self, *words: Any) -> Any:
@@ -72,7 +72,7 @@ class Pipe:
         self.send({"ask": list(words)})
         answer = self.receive()
         if "fault" in answer:
-            raise remote.fault_of(answer)
+            raise process.fault_of(answer)
         return answer["answer"]
 
 
@@ -130,7 +130,7 @@ class RemoteMap:
 
 def portions(camera: Camera, kind: str, count: int) -> list[slice]:
     """Returns poses in their order, as many together as one answer may hold; one empty part for none."""
-    size = max(1, _PORTION_BYTES // max(1, remote.drawn_bytes(kind, camera, 1)))
+    size = max(1, _PORTION_BYTES // max(1, process.drawn_bytes(kind, camera, 1)))
     return [slice(start, start + size) for start in range(0, max(1, count), size)]
 
 
@@ -218,7 +218,7 @@ def main() -> None:
         try:
             pipe.send({"done": offered[name](*values)})
         except LodbenchError as fault:
-            pipe.send(remote.fault_message(fault))
+            pipe.send(process.fault_message(fault))
 
 
 if __name__ == "__main__":

@@ -15,7 +15,7 @@ from lodbench import errors
 from lodbench.citymap import CityMap
 from lodbench.datasets.query import Query, Reference
 from lodbench.geometry import Camera, Pose
-from lodbench.harness import remote
+from lodbench.harness.remote import process
 from lodbench.methods.protocol import Estimate, Streams, Workspace
 from lodbench.storage.paths import path_name
 
@@ -80,7 +80,7 @@ class About:
             )
         )
         if not is_sound:
-            raise remote.MalformedMessage("the method's process wrote no description of the method")
+            raise process.MalformedMessage("the method's process wrote no description of the method")
         return cls(**values)
 
 
@@ -108,7 +108,7 @@ class RemoteMethod:
 
     def __init__(self, settings: Mapping[str, Any], runner: RunnerParams, tilt: str = "prior") -> None:
         self._settings, self._runner, self._tilt = dict(settings), runner, tilt
-        self._child: remote.Child | None = None
+        self._child: process.Child | None = None
         self._known_map: CityMap | None = None
         self._prepared_in: tuple[Sequence[Reference], Path] | None = None
         about = self._start()
@@ -140,7 +140,7 @@ class RemoteMethod:
         self._known_map = None
         try:
             self._send_map(city_map)
-        except remote.ProcessFault as fault:
+        except process.ProcessFault as fault:
             raise errors.ConfigError(f"method={self.name} cannot prepare: {fault}.") from fault
 
     def localize(self, query: Query, city_map: CityMap, streams: Streams) -> Estimate:
@@ -172,7 +172,7 @@ class RemoteMethod:
         # What this environment tells its Python is no matter of the other's.
         kept = {k: v for k, v in os.environ.items() if not k.startswith("PYTHON")}
         # -P: nothing is imported from the folder that this was started in; plug-ins are installed there.
-        child = self._child = remote.Child([cast("str", self._runner.python), "-P", "-m", _MODULE], kept)
+        child = self._child = process.Child([cast("str", self._runner.python), "-P", "-m", _MODULE], kept)
         weakref.finalize(self, child.close)
         self._known_map = None
         try:
@@ -180,9 +180,9 @@ class RemoteMethod:
                 ["make", self._settings, self._tilt], _nothing, max(_START_S, self._runner.timeout_s)
             )
             return About.of(made)
-        except (remote.ProcessFault, remote.MalformedMessage) as fault:
+        except (process.ProcessFault, process.MalformedMessage) as fault:
             self.close()
-            raise remote.RunnerFault(
+            raise process.RunnerFault(
                 f"runner.python={self._runner.python}: {fault}.",
                 "lodbench must be installed there, and the method's package.",
             ) from fault
@@ -208,11 +208,11 @@ class RemoteMethod:
         assert self._child is not None  # noqa: S101
         try:
             message = self._child.call({"do": words}, answer, timeout_s)
-        except (remote.ProcessFault, errors.WorkersGone):
+        except (process.ProcessFault, errors.WorkersGone):
             self._child = None
             raise
         if "fault" in message:
-            raise remote.fault_of(message)
+            raise process.fault_of(message)
         return message.get("done")
 
 
@@ -243,7 +243,7 @@ def answered(words: list[Any], query: Query | None, city_map: CityMap, streams: 
         return query.segment(_pose(*values))
     if kind == "true_pixels" and query is not None and query.true_pixels is not None:
         return query.true_pixels(np.asarray(values[0], dtype=np.float64))
-    if kind == "draw" and values and values[0] in remote.KINDS:
+    if kind == "draw" and values and values[0] in process.KINDS:
         return _drawn(city_map, *values)
     raise errors.LodbenchError(f"there is no {kind!r} to ask for")
 
@@ -258,7 +258,7 @@ def _drawn(city_map: CityMap, kind: str, named: dict[str, Any], camera: Any, *ar
     if not isinstance(camera, Camera) or not arguments:
         raise errors.RenderingError(f"{kind} is requested with a camera and poses")
     views = 1 if kind == "render" else len(arguments[0])
-    if not 0 <= remote.drawn_bytes(kind, camera, views) <= _MOST_BYTES:
+    if not 0 <= process.drawn_bytes(kind, camera, views) <= _MOST_BYTES:
         raise errors.RenderingError(
             f"{views} views of {camera.width} x {camera.height} are too many at a time"
         )

@@ -17,8 +17,8 @@ from hypothesis import strategies as st
 
 from lodbench.errors import RenderingError, WorkersGone
 from lodbench.geometry import Camera, Pose
-from lodbench.harness.remote import Child, MalformedMessage, ProcessFault, packed, unpacked
 from lodbench.harness.remote.child import Pipe
+from lodbench.harness.remote.process import Child, MalformedMessage, ProcessFault, packed, unpacked
 
 pytestmark = pytest.mark.attack
 

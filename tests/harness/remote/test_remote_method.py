@@ -12,10 +12,10 @@ from lodbench.cli import main
 from lodbench.errors import ConfigError, LodbenchError, QueryFault
 from lodbench.geometry import Camera
 from lodbench.harness.conformance.trial import streams_of
-from lodbench.harness.remote import KINDS, packed
 from lodbench.harness.remote import child as child_module
 from lodbench.harness.remote.child import RemoteMap
 from lodbench.harness.remote.method import RemoteMethod, RunnerParams, answered
+from lodbench.harness.remote.process import KINDS, packed
 from lodbench.methods import Estimate
 from lodbench.methods.localize import localize_query
 from lodbench.methods.protocol import Workspace
