@@ -185,7 +185,7 @@ class Camera:
         cx: Principal point x, pixels.
         cy: Principal point y, pixels.
         distortion: Parameters of the lens, in COLMAP's order; empty for a pinhole.
-        lens: Name of the lens's formula, one of ``lens.LENSES``.
+        lens: Name of the lens's formula, one of ``LENSES``.
     """
 
     width: int
