@@ -251,7 +251,7 @@ def _runners() -> Iterator[tuple[str, Any, Try]]:
 
     def made(tree: Any) -> None:
         said = tree if isinstance(tree, dict) else {"done": tree}
-        with patch("lodbench.harness.remote.method.Child", type("Told", (_Told,), {"said": said})):
+        with patch("lodbench.harness.remote.process.Child", type("Told", (_Told,), {"said": said})):
             method = RemoteMethod({"name": "kit"}, RunnerParams("subprocess", "python"))
             method.close()
 

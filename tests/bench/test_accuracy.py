@@ -169,7 +169,7 @@ class TestReport:
     ).assign(method="lodlocv2", seed=0, seconds=0.5)
 
     def test_failures_count(self):
-        truth, prior = (block.found for block in blocks_of(self.QUERIES))
+        truth, prior = (block.summary for block in blocks_of(self.QUERIES))
         assert truth.recall["2m-2deg"] == 50
         assert prior.recall["3m-3deg"] == 50
         assert prior.num_failed == 1

@@ -77,5 +77,5 @@ def test_it_is_symmetric_and_sums(one, other):
     ahead, back = match_instances(one, other, 1), match_instances(other, one, 1)
     assert (ahead.matched, ahead.iou_sum) == (back.matched, pytest.approx(back.iou_sum))
     both = ahead + back
-    assert both.found == both.true
-    assert ahead.matched <= min(ahead.found, ahead.true)
+    assert both.predicted == both.true
+    assert ahead.matched <= min(ahead.predicted, ahead.true)

@@ -189,7 +189,7 @@ def test_risk_by_hand():
 
 def test_certainty_falls_into_the_last_bin():
     (only,) = calibrate([1.0, 1.0], [True, False]).bins
-    assert (only.low, only.high, only.count, only.found) == (0.9, 1.0, 2, 0.5)
+    assert (only.low, only.high, only.count, only.hit_share) == (0.9, 1.0, 2, 0.5)
 
 
 def test_nothing_to_judge():

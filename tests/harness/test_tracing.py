@@ -309,4 +309,4 @@ def test_a_real_roof_comes_nearer_to_the_given_map(shared_data):
     assert building.roof.height == pytest.approx(height, abs=0.6)
     assert np.sqrt(np.mean(np.sum((building.roof.corners - corners[:, :2]) ** 2, axis=1))) < 0.8
     assert building.ground == pytest.approx(0.42, abs=0.4)
-    assert building.roof.found > 0.9
+    assert building.roof.matched_share > 0.9
