@@ -235,10 +235,10 @@ def test_a_flight_is_localised_as_by_the_command(capsys, tmp_path, flight):  # n
     assert main([*words, "--out", str(tmp_path / "out"), "--json"]) == 0
     expected = json.loads(capsys.readouterr().out)
     answers = lodbench.localize_flight(flight.photos, flight.city, masks=flight.masks, out=tmp_path / "again")
-    assert [answer.found.to_json()["pose"] for answer in answers.photos] == [
+    assert [answer.localized.to_json()["pose"] for answer in answers.photos] == [
         each["pose"] for each in expected
     ]
-    assert [answer.found.probability for answer in answers.photos] == [
+    assert [answer.localized.probability for answer in answers.photos] == [
         each["probability"] for each in expected
     ]
     assert answers.table.read_text() == (tmp_path / "out" / "localized.csv").read_text()

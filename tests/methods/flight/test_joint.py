@@ -13,7 +13,7 @@ from lodbench.estimation.outline_alignment import Aligner
 from lodbench.evaluation import pose_error
 from lodbench.geometry.camera import CALIBRATED, MAKER, STATED, UNKNOWN, CameraSigmas
 from lodbench.geometry.pose import pose_from_vector, vector_from_pose
-from lodbench.methods.flight import FlightMethod, FlightParams, method, photo_terms
+from lodbench.methods.flight import FlightMethod, FlightParams, aligning, photo_terms
 from lodbench.methods.flight.aligning import align, ends_of, restarted
 from lodbench.methods.flight.joint import State, photo_covariance, shared_covariance, solve
 from lodbench.methods.flight.photo_terms import LENS, PhotoTerms, RoofParts, flight_terms
@@ -382,6 +382,6 @@ def test_what_some_photos_of_a_long_flight_err_by_moves_not_all_of_it(city_map, 
     alone = places(0)
     monkeypatch.setattr("lodbench.methods.flight.aligning._MOST_PHOTOS", 3)
     undisturbed = places(1)
-    monkeypatch.setattr(method, "align", some_end_aside)
+    monkeypatch.setattr(aligning, "align", some_end_aside)
     assert places(1) == pytest.approx(undisturbed, abs=1e-9)
     assert np.abs(undisturbed - alone).max() < 0.1
