@@ -69,6 +69,8 @@ def read_settings(text: str) -> dict[str, Any]:
 def _not_of_its_kind(name: str, reason: str) -> ConfigError:
     """Returns the fault of a setting whose value OmegaConf does not take for the reason that it gives."""
     match = _NOT_CONVERTED.fullmatch(reason)
+    if match is None and "to Dict[" in reason:
+        return ConfigError(f"`{name}` holds settings.", f"Write `{name}.KEY=VALUE`.")
     if match is None:
         return ConfigError(f"`{name}`: {reason}")
     kind, example = _KINDS[match["kind"]]

@@ -234,8 +234,9 @@ def textured_model(model: CityModel, hint: str = "Leave out --textures.") -> Tex
     polygons = select_polygons(model.polygons, np.flatnonzero(is_finest))
     picture, uv = polygons.picture, polygons.uv
     if model.pictures is None or picture is None or uv is None or not (picture >= 0).any():
-        stated = "" if model.pictures is None else "; ".join(model.pictures.notes)
-        raise DatasetError(f"{model.source} has no surface with a picture.", stated or hint)
+        notes = () if model.pictures is None else model.pictures.notes
+        stated = f"Left out: {'; '.join(notes[:3])}." if notes else hint
+        raise DatasetError(f"{model.source} has no surface with a picture.", stated)
     is_kept = (picture >= 0) | ~_lies_on_a_picture(polygons, picture)
     polygons = select_polygons(polygons, np.flatnonzero(is_kept))
     picture, uv = picture[is_kept], np.asarray(polygons.uv)

@@ -13,6 +13,7 @@ import warnings
 from collections import Counter
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
+from hashlib import sha256
 from pathlib import Path
 from typing import Any, NamedTuple, TypeVar
 from urllib.parse import unquote
@@ -248,6 +249,9 @@ def write_pictures(model: CityModel, target: Path) -> WrittenPictures:
             stem = _NOT_IN_NAMES.sub("_", path.stem)[:_MAX_STEM].strip("_")
             name = "_".join(filter(None, (f"{len(written) + 1:04d}", stem))) + suffix
             storage.make_folder(folder)
+            if (folder / name).exists() and (folder / name).read_bytes() != content:
+                # Of another file of this stem, as town.gml has beside town.city.json.
+                name = f"{Path(name).stem}_{sha256(content).hexdigest()[:8]}{suffix}"
             storage.write_bytes(folder / name, content)
             # As a link, in which % begins a code.
             written[path] = f"{folder.name}/{name}".replace("%", "%25")

@@ -24,7 +24,7 @@ from lodbench.bench import (
 from lodbench.bench.city import CityOptions, measure_city
 from lodbench.citymodel.scene import Scene
 from lodbench.cli import bench_views
-from lodbench.cli.options import default_segmenter, option_pairs, segmenter_of
+from lodbench.cli.options import default_segmenter, segmenter_of, setting_pairs
 from lodbench.cli.parser import Parser
 from lodbench.datasets.folder import FolderParams, city_beside, open_folder, require_one_flight
 from lodbench.datasets.inputs import Input, declared_inputs
@@ -247,7 +247,7 @@ def _methods(options: RealWords, width: UniformPrior) -> dict[str, Method]:
                 f"--method-option {word} names none of the methods {named}.",
                 f"Write --method-option {next(iter(settings))}.KEY=VALUE.",
             )
-        settings[name] |= option_pairs([setting])
+        settings[name] |= setting_pairs([setting])
     return {
         " ".join([name, *(f"{key}={value}" for key, value in given.items())]): configure_method(
             {**given, "name": name}

@@ -19,9 +19,9 @@ from lodbench.cli.options import (
     PlaceOptions,
     PriorOptions,
     city_settings,
-    option_pairs,
     require_one_mask_source,
     segmenter_of,
+    setting_pairs,
 )
 from lodbench.cli.parser import Parser
 from lodbench.errors import ConfigError, DatasetError, LodbenchError, Option, Words, nearest_names
@@ -285,8 +285,11 @@ def _method(options: LocalizeOptions, masks: Path | None) -> Method:
     by_pixels = "region" if options.method_option else _BY_PIXELS
     alone = _BY_MASK if named or masks is not None else by_pixels
     name = options.method or (alone if options.is_one or options.each_alone else "flight")
-    configured = configure_method({**option_pairs(options.method_option), "name": name})
+    configured = configure_method({**setting_pairs(options.method_option), "name": name})
     method = options.prior.applied_to(configured).make()
+    if "reconstruction" in method.requires and options.reconstruction is None:
+        hint = "Give several photos, or a folder, and `--reconstruction COLMAP_MODEL`."
+        raise ConfigError(f"Method {method.name} needs a reconstruction of the flight.", hint)
     takes_mask = "mask" in method.requires
     makes_mask = "mask_on_demand" in method.requires and not (options.mask or options.masks)
     if named and not takes_mask and not makes_mask:

@@ -108,6 +108,24 @@ def option_pairs(words: Sequence[str]) -> dict[str, Any]:
     return dict(map(_pair, words))
 
 
+def setting_pairs(words: Sequence[str]) -> dict[str, Any]:
+    """Returns settings written as ``key=value``, those of a group (``settings.single=region``) in a mapping.
+
+    Raises:
+        ConfigError: One has no value, or is a group and a value at once.
+    """
+    settings: dict[str, Any] = {}
+    for key, value in option_pairs(words).items():
+        *groups, name = key.split(".")
+        inner = settings
+        for group in groups:
+            inner = inner.setdefault(group, {})
+            if not isinstance(inner, dict):
+                raise ConfigError(f"The option {group!r} has a value of its own.", f"Leave {key!r} out.")
+        inner[name] = value
+    return settings
+
+
 def _pair(word: str) -> tuple[str, Any]:
     """Returns the key and value of ``key=value``: a number, list, true, false or null; else text."""
     key, equals, text = word.partition("=")

@@ -76,9 +76,9 @@ _WORDS = {
     Input.TILT: ("a measured pitch and roll of the priors", "Take a method that finds them."),
     Input.HEIGHT: ("a measured height of the priors", "Take a method that finds it."),
     Input.RECONSTRUCTION: (
-        "poses in a reconstruction of the flight",
-        "Put a COLMAP model of the photos in each split's folder reconstruction (of several flights: "
-        "reconstruction/SEQUENCE), or set `dataset.reconstruction=true` of real_flights, "
+        "poses of its photos in a reconstruction",
+        "Put a COLMAP model of the photos, under their names, in each split's folder reconstruction (of "
+        "several flights: reconstruction/SEQUENCE), or set `dataset.reconstruction=true` of real_flights, "
         "`dataset.reconstruct=true` of flights.",
     ),
     Input.TRUE_PIXELS: ("true poses", "Take another matcher than the oracle."),

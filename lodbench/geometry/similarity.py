@@ -88,7 +88,10 @@ def fit_similarity(
     )
     least = _SAME_PLACE * (1.0 + float(np.abs([middle, own_middle]).max()))
     if min(reach, own_reach) <= least:
-        raise LodbenchError("All cameras are in one place, which leaves the scale open.")
+        raise LodbenchError(
+            "All cameras are in one place, which leaves the scale open.",
+            "Take a reconstruction of photos from several places.",
+        )
     scale = reach / own_reach
 
     def residuals(numbers: Floats) -> Floats:

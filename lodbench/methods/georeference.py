@@ -73,9 +73,13 @@ class Georeference:
     def __init__(self, params: GeoreferenceParams | None = None) -> None:
         self.params = params or GeoreferenceParams()
         name = self.params.inner
+        if "name" in self.params.settings:
+            raise ConfigError("`method.settings.name` is not a setting.", "Set `method.inner=NAME`.")
         inner = configure_method({**self.params.settings, "name": name}, "method.settings").make()
-        if not isinstance(inner, SupportsFlights):
-            raise ConfigError(f"`method.inner={name}` solves no flights.", "Leave `method.inner` out.")
+        if not isinstance(inner, SupportsFlights) or isinstance(inner, Georeference):
+            raise ConfigError(
+                f"`method.inner={name}` finds no poses of a flight's photos.", "Leave `method.inner` out."
+            )
         self.inner = inner
         self._needs_mask = Input.MASK in declared_inputs(inner, "requires", {Input.MASK})
         self.requires = declared_inputs(inner, "requires", {Input.MASK}) | {Input.RECONSTRUCTION}
@@ -124,7 +128,9 @@ class Georeference:
         }
         findings = {**findings, PLACEMENT: placement}
         if len(used) < FEWEST_POSES:
-            return FlightEstimate([_too_few(placement)] * len(queries), findings)
+            # Of fewer the inner method knows nothing.
+            count = len(used) if len(usable) >= FEWEST_POSES else len(usable)
+            return FlightEstimate([_too_few(count, left_out, queries)] * len(queries), findings)
         own = [_own_pose(queries[row]) for row in used]
         fitted = _fitted(own, list(used.values()), city_map.scene.origin)
         placement |= _values_of(fitted)
@@ -179,13 +185,10 @@ def _own_pose(query: Query) -> Pose:
     return query.reconstructed
 
 
-def _too_few(placement: Mapping[str, Any]) -> QueryFault:
-    used, left_out = len(placement["used"]), placement["left_out"]
-    reasons = "; ".join(f"{name}: {reason}" for name, reason in left_out[:3])
-    return QueryFault(
-        f"{used} of {used + len(left_out)} photos of the flight can be used, and {FEWEST_POSES} are needed: "
-        f"{reasons}"
-    )
+def _too_few(count: int, left_out: Mapping[int, str], queries: Sequence[Query]) -> QueryFault:
+    reasons = "; ".join(f"{queries[row].name}: {reason}" for row, reason in list(left_out.items())[:3])
+    needed = f"{FEWEST_POSES} are needed{': ' * bool(reasons)}{reasons}"
+    return QueryFault(f"{count} of {len(queries)} photos of the flight can be used, and {needed}")
 
 
 def _values_of(fitted: FittedSimilarity) -> dict[str, Any]:

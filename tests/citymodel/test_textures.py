@@ -138,6 +138,13 @@ def test_names_of_files_that_mean_something_in_xml_or_in_links(ending: str, tmp_
     assert spots_of(read_city_model(target, options=OPTIONS)) == expected()
 
 
+def test_files_of_one_stem_keep_their_own_pictures(tmp_path: Path) -> None:
+    sources = {"a.gml": write_town(tmp_path / "light", 200), "a.city.json": write_town(tmp_path / "dark", 60)}
+    targets = [convert(source, tmp_path / "out" / name) for name, source in sources.items()]
+    for target, colour in zip(targets, (200, 60), strict=True):
+        assert spots_of(read_city_model(target, options=OPTIONS)) == expected(colour)
+
+
 def test_a_long_way_round(tmp_path: Path) -> None:
     path = write_town(tmp_path)
     for n, ending in enumerate((".city.json", ".gml", ".city.jsonl", ".xml", ".city.json")):

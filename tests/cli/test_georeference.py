@@ -276,7 +276,7 @@ def test_a_run_places_photos_without_masks_as_well_and_says_where_the_model_lies
     root = dataset_of(case, tmp_path / "own", COUNT - 1)
     words = ["dataset=folder", f"dataset.root={root}", f"city={case.city}", f"paths.runs={tmp_path / 'runs'}"]
     assert main(["run", "method=georeference", *words]) == 2
-    assert "method=georeference needs poses in a reconstruction of the flight" in capsys.readouterr().err
+    assert "method=georeference needs poses of its photos in a reconstruction" in capsys.readouterr().err
     shutil.copytree(case.model, root / "reconstruction")
     assert main(["run", "method=georeference", *words]) == 0
     (run,) = (tmp_path / "runs").glob("*/georeference/*")

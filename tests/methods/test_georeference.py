@@ -155,7 +155,9 @@ def test_a_flight_of_which_too_few_are_found_has_no_answer_and_says_why(city_map
     inner = Known(answers_at(truth))
     assert "q0: no reconstruction has a pose of it" in solved(inner, bare, city_map).estimates[0].message
     assert inner.given == []
-    with pytest.raises(QueryFault, match="0 of 1 photos"):
+    bare[0] = replace(bare[0], reconstructed=flight(truth, similarity_of(3))[0].reconstructed)
+    assert solved(inner, bare, city_map).estimates[0].message.startswith("1 of 4 photos")
+    with pytest.raises(QueryFault, match=r"1 of 1 photos of the flight can be used, and 3 are needed$"):
         Georeference().localize(bare[0], city_map, partial(random_stream, 0, "q"))
 
 
@@ -191,7 +193,9 @@ def test_a_pose_s_covariance_is_that_of_similarities_drawn_from_their_own():
 @pytest.mark.parametrize(
     ("params", "message"),
     [
-        ({"inner": "region"}, "solves no flights"),
+        ({"inner": "region"}, "finds no poses"),
+        ({"inner": "georeference"}, "finds no poses"),
+        ({"settings": {"name": "region"}}, "is not a setting"),
         ({"settings": {"singel": "region"}}, "method.settings.singel"),
         ({"inner": "flihgt"}, "flihgt"),
     ],
