@@ -201,7 +201,7 @@ class MaskQualityOptions:
     """What to measure."""
 
     data: Path  # training set with photos and masks, or a folder of such sets; all splits count
-    # The same set with ``occluders_in_mask=true``: masks of what trees and cars leave visible; None to
+    # The same set with ``occluders_in_mask=true``: masks without what trees and cars cover; None to
     # leave the ceiling out.
     visible: Path | None = None
     # Views with fewer buildings in them do not count: one wrong shed halves their IoU.

@@ -318,7 +318,7 @@ def _read_parquet(
     return (json.dumps(crs) if isinstance(crs, dict) else crs), geometries, table
 
 
-# Of an outline less than this share that no part covers is what drawing leaves.
+# Parts that leave less than this share of an outline cover it: outlines are drawn no more precisely.
 _LEAST_REST = 0.02
 # Tags that columns of heights, undersides, roofs and places are made of.
 _TAGS = (

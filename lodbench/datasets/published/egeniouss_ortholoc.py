@@ -76,7 +76,8 @@ def open_egeniouss(params: EgenioussParams) -> Dataset:
     """Returns egenioussBench, with poses in the coordinates of its city model.
 
     Raises:
-        DatasetError: Parts are missing or malformed, or what the documentation leaves open is not decided.
+        DatasetError: Parts are missing or malformed, or a setting is missing that the documentation does not
+            define.
         ConfigError: A setting is unknown.
     """
     from lodbench.datasets.own import find_photo

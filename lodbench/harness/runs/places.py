@@ -34,7 +34,7 @@ if TYPE_CHECKING:
     import pandas as pd
 _COLUMNS = ("photo", "split", *SURVEY_COLUMNS, "probability", "trust", "crs", "failure")
 Floats = NDArray[np.float64]
-# What runs of version 0.1 call changes of the map; whether photos determine a constant they call told.
+# Keys of version 0.1 for changes of the map; its key of whether photos determine a constant is ``told``.
 _KINDS_OF_0_1 = {"gone": "demolished", "missing": "unmapped"}
 
 

@@ -131,11 +131,13 @@ def _terms(
 ) -> PhotoTerms | None:
     """Returns what one photo's edges say, given the numbers of the parts of roofs and feet of its points."""
     sigma_px = _SIGMA_PX if reach_px is None else max(_SIGMA_PER_REACH * reach_px, _SIGMA_PX)
-    tops, feet = numbers
+    roof_parts, foot_parts = numbers
     # Lines are of roofs as drawn: they are laid where the heights found so far have them.
     points = lines.points.copy()
-    lifted_m = roofs.heights_m[tops] - roofs.drawn_m[lines.buildings]
-    points[:, 2] += lines.relative_heights * lifted_m + (1.0 - lines.relative_heights) * roofs.heights_m[feet]
+    lifted_m = roofs.heights_m[roof_parts] - roofs.drawn_m[lines.buildings]
+    points[:, 2] += (
+        lines.relative_heights * lifted_m + (1.0 - lines.relative_heights) * roofs.heights_m[foot_parts]
+    )
     laid = project_lines(points, lines.along, photo.camera, vector, errors)
     size = np.array([photo.camera.width, photo.camera.height])
     inside = ((laid.pixels > _BORDER_PX) & (laid.pixels < size - _BORDER_PX)).all(axis=1)
@@ -147,14 +149,16 @@ def _terms(
     rises, up = lines.relative_heights[inside], laid.by_place[inside, 2]
     camera, none = laid.by_camera[inside], np.zeros(len(pixels))
     slopes = np.column_stack([camera[:, :6], none, up * rises, up * (1.0 - rises), camera[:, 6:], none])
-    seen = Residuals(pixels, -distances, slopes, chances, lines.buildings[inside], lines.points[inside, :2])
+    residuals = Residuals(
+        pixels, -distances, slopes, chances, lines.buildings[inside], lines.points[inside, :2]
+    )
     near = distances[chances > 0.5]
     spread_px = 1.4826 * float(np.median(np.abs(near))) if len(near) else _NOISE_PX[1]
     noise_px = float(np.clip(spread_px, *_NOISE_PX))
     return summed_up(
-        seen,
+        residuals,
         lines.buildings[inside],
-        (tops[inside], feet[inside]),
+        (roof_parts[inside], foot_parts[inside]),
         Fit(*[float(chances.mean())] * 2),
         (noise_px, np.maximum(chances, _LEAST_WEIGHT)),
         _LENGTHS_PX,
