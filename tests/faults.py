@@ -106,14 +106,14 @@ NO_THREADS = {
     "JE_ARROW_MALLOC_CONF": "background_thread:false",
 }
 # A fork that waits for ever all the same ends, and says where.
-_PATIENCE_S = 300
+_TIMEOUT_S = 300
 
 
 def apart(work: Callable[[], int]) -> int:
     """Returns the exit code of work done in a fork of this process, which has no threads."""
     child = os.fork()
     if child == 0:
-        faulthandler.dump_traceback_later(_PATIENCE_S, exit=True, file=2)
+        faulthandler.dump_traceback_later(_TIMEOUT_S, exit=True, file=2)
         code = 99
         try:
             code = work()

@@ -28,7 +28,7 @@ def visible_points(
 
     Args:
         city_map: Draws the edges.
-        camera: Pinhole at the size that visibility is judged at.
+        camera: Pinhole at the size that visibility is decided at.
         pose: From where.
         spacing_m: Greatest distance between neighbours on an edge; ends are always taken.
         most: At most so many points, chosen at random where there are more.

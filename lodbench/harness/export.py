@@ -27,7 +27,7 @@ from lodbench.harness.runs.stored import StoredRun
 from lodbench.photos.map_frame import MapFrame
 from lodbench.photos.pictures import read_picture
 from lodbench.plugins import blaming, load_plugin
-from lodbench.reporting.answers import trust_of
+from lodbench.reporting.answers import trust_label
 from lodbench.reporting.overlays import ESTIMATE_COLOUR, PRIOR_COLOUR, TRUTH_COLOUR
 from lodbench.storage import make_folder, scratch_folder, write_bytes, write_text
 from lodbench.storage.disk import disk
@@ -371,7 +371,11 @@ def _features(run: StoredRun, frame: MapFrame) -> list[dict[str, Any]]:
     features = []
     for key, row in run.queries.iterrows():
         prediction = run.predictions[str(key)]
-        stated: dict[str, Any] = {"name": row["query"], "split": row["split"], "trust": trust_of(prediction)}
+        stated: dict[str, Any] = {
+            "name": row["query"],
+            "split": row["split"],
+            "trust": trust_label(prediction),
+        }
         numbers = (
             ("score", "probability", "translation_error_m", "rotation_error_deg")
             if key in run.poses

@@ -69,14 +69,14 @@ def _missing_library(message: str) -> str | None:
 
 
 # A first context takes a second or two; a driver that is silent for this long hangs.
-_PATIENCE_S = 60.0
+_TIMEOUT_S = 60.0
 _TRIAL = (sys.executable, "-m", "lodbench.rendering.backends")
 _OTHER_WAYS = "See lodbench doctor --thorough; renderer=open3d and renderer=raster need no GL."
 
 _is_tried = threading.Event()
 
 
-def require_driver(patience_s: float = _PATIENCE_S) -> None:
+def require_driver(timeout_s: float = _TIMEOUT_S) -> None:
     """Makes sure, once per process, that the GL driver draws and does not hang.
 
     Raises:
@@ -85,11 +85,9 @@ def require_driver(patience_s: float = _PATIENCE_S) -> None:
     if _is_tried.is_set():
         return
     try:
-        done = subprocess.run(_TRIAL, capture_output=True, text=True, timeout=patience_s)  # noqa: S603
+        done = subprocess.run(_TRIAL, capture_output=True, text=True, timeout=timeout_s)  # noqa: S603
     except subprocess.TimeoutExpired:
-        raise RenderingError(
-            f"The GL driver gave no answer within {patience_s:.0f} s.", _OTHER_WAYS
-        ) from None
+        raise RenderingError(f"The GL driver gave no answer within {timeout_s:.0f} s.", _OTHER_WAYS) from None
     if done.returncode < 0:
         name = signal.Signals(-done.returncode).name
         raise RenderingError(f"The GL driver crashes ({name}).", _OTHER_WAYS)
@@ -110,8 +108,8 @@ class Watch:
     A driver that hangs cannot be interrupted; all that was finished before is on disk by then.
     """
 
-    def __init__(self, patience_s: float = _PATIENCE_S, step_s: float = 1.0) -> None:
-        self._patience_s = patience_s
+    def __init__(self, timeout_s: float = _TIMEOUT_S, step_s: float = 1.0) -> None:
+        self._timeout_s = timeout_s
         self._step_s = step_s
         self._since: float | None = None
         self._thread: threading.Thread | None = None
@@ -132,9 +130,9 @@ class Watch:
         while True:
             time.sleep(self._step_s)
             since = self._since
-            if since is not None and time.monotonic() - since > self._patience_s:
+            if since is not None and time.monotonic() - since > self._timeout_s:
                 sys.stderr.write(
-                    f"Error: The GL driver has not answered for {self._patience_s:g} s; giving up.\n"
+                    f"Error: The GL driver has not answered for {self._timeout_s:g} s; giving up.\n"
                     f"{_OTHER_WAYS}\n"
                 )
                 sys.stderr.flush()

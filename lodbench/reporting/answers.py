@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from lodbench.evaluation.predictions import Prediction
 from lodbench.geometry import Pose
 from lodbench.geometry.angles import look_from_rotation
-from lodbench.methods.region.trust import SIGNS_STAGE, ConfidenceFeatures, contradictions
+from lodbench.methods.region.trust import CONFIDENCE_STAGE, ConfidenceFeatures, contradictions
 from lodbench.reporting.aligned_text import format_columns, plain_text
 from lodbench.reporting.table_heads import finite_text
 
@@ -63,13 +63,13 @@ def format_answers(queries: pd.DataFrame, predictions: Mapping[str, Prediction])
     return (
         f"No ground truth to compare with; the poses themselves:\n\n{format_columns([head, *lines])}\n\n"
         f"{answered} of {len(lines)} queries have an answer: "
-        f"{trust_counts(trust_of(predictions[str(key)]) for key in queries.index)}. "
+        f"{trust_counts(trust_label(predictions[str(key)]) for key in queries.index)}. "
         f"Trust {basis if is_said else 'is not known: this method gives no probability'}.\n"
         + "".join(f"{plain_text(note)}\n" for note in notes)
     )
 
 
-def trust_of(prediction: Prediction) -> str:
+def trust_label(prediction: Prediction) -> str:
     """Returns how far an answer may be trusted, in a word; "-" where nothing tells."""
     if prediction.pose is None:
         return "failed"
@@ -95,7 +95,7 @@ def is_trusted(probability: float | None, score: float | None, has_mask: bool) -
 def untrusted_note(predictions: Iterable[Prediction]) -> str:
     """Returns a line that says how many poses are unreliable, and what to do; "" if none."""
     answered = [answer for answer in predictions if answer.pose is not None]
-    count = sum(trust_of(answer) == UNTRUSTED for answer in answered)
+    count = sum(trust_label(answer) == UNTRUSTED for answer in answered)
     if not count:
         return ""
     has_masks = any(answer.mask_png for answer in answered)
@@ -149,7 +149,7 @@ def percent_text(probability: float) -> str:
 
 
 def trust_counts(words: Iterable[str]) -> str:
-    """Returns how many answers there are of each word of ``trust_of``.
+    """Returns how many answers there are of each word of ``trust_label``.
 
     Example:
         >>> trust_counts(["good", "do not trust", "doubtful", "doubtful"])
@@ -166,7 +166,7 @@ def _cells(key: str, answer: Prediction) -> list[str]:
         place = [f"{value:z.2f}" for value in (*answer.pose.center, *look)]
     score = finite_text(math.nan if answer.score is None else answer.score, ".3f")
     sure = "-" if answer.probability is None else probability_text(answer.probability, 3)
-    return [plain_text(key), *place, score, sure, trust_of(answer)]
+    return [plain_text(key), *place, score, sure, trust_label(answer)]
 
 
 def why_of(answer: Prediction) -> tuple[str, ...]:
@@ -176,7 +176,7 @@ def why_of(answer: Prediction) -> tuple[str, ...]:
     # Of the upper triangle, row by row.
     variances = np.array(answer.covariance)[[0, 6, 11, 15, 18, 20]] if answer.covariance else None
     return reasons_for_doubt(
-        trust_of(answer),
+        trust_label(answer),
         answer.pose,
         answer.notes,
         variances,
@@ -201,7 +201,7 @@ def reasons_for_doubt(
     """Returns why an answer is not to be trusted fully, after its method's notes; empty for neither.
 
     Args:
-        trust: In a word (``trust_of``); where that is good, or nothing is known, only notes are returned.
+        trust: In a word (``trust_label``); where that is good, or nothing is known, only notes are returned.
         pose: The answer.
         notes: Of the method.
         variances: (6,) of x, y, z, square metres, and of three angles, square degrees; or None.
@@ -218,7 +218,7 @@ def reasons_for_doubt(
         reasons.append(f"IoU of mask and model only {math.floor(100 * overlap) / 100:.2f}")
     reasons += _second_best(pose, alternatives, alternative_probabilities, trace)
     reasons += [] if variances is None else _uncertain(np.sqrt(np.maximum(variances, 0.0)))
-    features = trace.get(SIGNS_STAGE, ())
+    features = trace.get(CONFIDENCE_STAGE, ())
     if len(features) == len(ConfidenceFeatures._fields):
         reasons += contradictions(ConfidenceFeatures(*features))
     return tuple(reasons) or (_NO_SINGLE,)

@@ -8,7 +8,7 @@ import pytest
 from lodbench.evaluation.metrics import NO_TRUTH, queries_frame
 from lodbench.evaluation.predictions import Prediction
 from lodbench.geometry import EulerAngles, Pose
-from lodbench.methods.region.trust import SIGNS_STAGE
+from lodbench.methods.region.trust import CONFIDENCE_STAGE
 from lodbench.reporting.answers import (
     DOUBTFUL,
     GOOD,
@@ -18,7 +18,7 @@ from lodbench.reporting.answers import (
     percent_text,
     probability_text,
     trust_counts,
-    trust_of,
+    trust_label,
     trust_word,
     why_of,
 )
@@ -30,7 +30,7 @@ POSE = Pose.from_euler(EulerAngles(40.0, 0.0, 170.0), [691512.25, 5335218.5, 655
     ("probability", "word"), [(0.97, "good"), (0.6, "doubtful"), (0.2, "do not trust"), (None, "-")]
 )
 def test_a_probability_becomes_a_word(probability, word):
-    assert trust_of(Prediction(POSE, probability=probability)) == word
+    assert trust_label(Prediction(POSE, probability=probability)) == word
 
 
 def test_every_query_has_a_line_and_failures_are_counted():
@@ -116,7 +116,7 @@ def test_a_mask_that_the_model_does_not_fill_is_a_reason():
 
 def test_what_the_lines_of_the_map_say_against_it_is_a_reason():
     def said(*signs):
-        return why_of(Prediction(DOUBTED, probability=0.6, covariance=SURE, trace={SIGNS_STAGE: signs}))
+        return why_of(Prediction(DOUBTED, probability=0.6, covariance=SURE, trace={CONFIDENCE_STAGE: signs}))
 
     assert said(0.9, 1.0, 150.0, 0.5, 0.0) == ("the method's own estimate: nothing single stands out",)
     assert said(0.9, 2.5, 20.0, 0.1, 0.1) == (

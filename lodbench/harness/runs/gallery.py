@@ -242,6 +242,6 @@ def _place_caption(verdict: Verdict, row: pd.Series[Any]) -> str:
     words += [] if math.isnan(row["score"]) else [f"score {row['score']:.3f}"]
     if prediction.probability is not None:
         words.append(f"probability {answers.percent_text(prediction.probability)}")
-    if answers.trust_of(prediction) != "-":
-        words.append(answers.trust_of(prediction))
+    if answers.trust_label(prediction) != "-":
+        words.append(answers.trust_label(prediction))
     return f"{row.name}: {'; '.join([', '.join(words), *answers.why_of(prediction)])}"

@@ -31,7 +31,7 @@ from lodbench.harness.runs.queries import prior_of
 from lodbench.harness.runs.stored import StoredRun
 from lodbench.rendering import Renderer, make_renderer
 from lodbench.reporting import overlays
-from lodbench.reporting.answers import percent_text, probability_text, trust_of
+from lodbench.reporting.answers import percent_text, probability_text, trust_label
 from lodbench.reporting.maps import Spot, draw_map
 from lodbench.reporting.page import Picture, markup, rendered
 from lodbench.storage import digest_of
@@ -362,7 +362,7 @@ def _answers(run: StoredRun, view: str) -> dict[str, Answer]:
             found.pose is not None,
             None if math.isnan(metres) else PoseError(float(metres), float(degrees)),
             0.0 if is_lost else found.probability,
-            trust_of(found),
+            trust_label(found),
             f"{view}#{quote(key)}" if view else "",
         )
     return answers

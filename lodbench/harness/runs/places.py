@@ -27,7 +27,7 @@ from lodbench.photos.pictures import read_picture
 from lodbench.rendering import make_renderer
 from lodbench.reporting import flight_words, maps
 from lodbench.reporting.aligned_text import count_of
-from lodbench.reporting.answers import percent_text, rounded_down, trust_of, why_of
+from lodbench.reporting.answers import percent_text, rounded_down, trust_label, why_of
 from lodbench.storage import hide_formula
 
 if TYPE_CHECKING:
@@ -67,7 +67,7 @@ def draw_places(
         prior, estimate, truth = map(place, _poses(verdict, entry, tilt, scene))
         answer = verdict.stored.predictions.get(entry.key)
         spots.append(
-            maps.Spot(entry.key, prior, estimate, truth, "-" if answer is None else trust_of(answer))
+            maps.Spot(entry.key, prior, estimate, truth, "-" if answer is None else trust_label(answer))
         )
     if scene is None:
         return maps.draw_map(spots, None, None)
@@ -113,7 +113,10 @@ def _facts(verdict: Verdict, key: str) -> dict[str, str]:
     row: pd.Series[Any] = verdict.stored.queries.loc[key]  # type: ignore[assignment]
     facts = {"error": _error(row, ERROR), "prior": _error(row, PRIOR_ERROR)}
     if answer is not None:
-        facts |= {"score": "" if answer.score is None else f"{answer.score:.3f}", "trust": trust_of(answer)}
+        facts |= {
+            "score": "" if answer.score is None else f"{answer.score:.3f}",
+            "trust": trust_label(answer),
+        }
         if answer.probability is not None:
             facts["sure"] = percent_text(answer.probability)
         facts["why"] = "; ".join(why_of(answer))
@@ -148,7 +151,7 @@ def survey_table(run: StoredRun, crs: str | None) -> pd.DataFrame:
         if pose is not None:
             row |= survey_row(pose, None if frame is None else frame.place_of(pose), answer.covariance)
         probability = None if answer.probability is None else rounded_down(answer.probability, 4)
-        row |= {"probability": probability, "trust": trust_of(answer), "crs": crs}
+        row |= {"probability": probability, "trust": trust_label(answer), "crs": crs}
         rows.append(row | {"failure": own_failure(query["failure"])})
     numbers = dict.fromkeys((*SURVEY_COLUMNS, "probability"), float)
     return pd.DataFrame(rows, index=run.queries.index, columns=list(_COLUMNS)).astype(numbers)
@@ -227,7 +230,7 @@ def _page_of_sequence(
                 spread,
                 answer.probability,
                 answer.score,
-                trust_of(answer),
+                trust_label(answer),
                 cast("Mapping[str, float | None]", surveyed[entry.key]),
                 why_of(answer),
             )

@@ -154,7 +154,7 @@ def _counts(predictions: Mapping[str, Prediction]) -> str:
     """Returns how many answers are good, doubtful and not to be trusted; "" where no probability is known."""
     if all(prediction.probability is None for prediction in predictions.values()):
         return ""
-    return f": {answers.trust_counts(map(answers.trust_of, predictions.values()))}"
+    return f": {answers.trust_counts(map(answers.trust_label, predictions.values()))}"
 
 
 def title_of(verdict: Verdict) -> str:
@@ -200,7 +200,7 @@ def _query_table(verdict: Verdict, tilt: str, crs: str | None) -> str:
     is_scored = has_truth(queries).any()
     stated = [verdict.stored.predictions.get(str(key)) for key in queries.index]
     frame = queries.assign(
-        trust=["-" if prediction is None else answers.trust_of(prediction) for prediction in stated],
+        trust=["-" if prediction is None else answers.trust_label(prediction) for prediction in stated],
         why=["" if prediction is None else "; ".join(answers.why_of(prediction)) for prediction in stated],
     )
     if not is_scored:

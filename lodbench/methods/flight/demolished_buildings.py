@@ -197,7 +197,7 @@ def views_of(queries: Sequence[Query], poses: Sequence[Pose], focal: float) -> l
     return views
 
 
-def gone_buildings(views: Sequence[View], city_map: CityMap) -> list[dict[str, Any]]:
+def demolished_buildings(views: Sequence[View], city_map: CityMap) -> list[dict[str, Any]]:
     """Returns the map's buildings that photos do not show, the surest first.
 
     Eq. (F23) of docs/methods/flight.md. Each with ``id``, ``probability``, the ``photos`` that should show it

@@ -19,14 +19,14 @@ from lodbench.methods.flight.aligning import Aligned
 from lodbench.methods.flight.demolished_buildings import (
     APART_DEG,
     apart_deg,
-    gone_buildings,
+    demolished_buildings,
     roof_middles,
     views_of,
 )
 from lodbench.methods.flight.params import FlightParams
 from lodbench.methods.flight.roof_edges import open_pictures
 from lodbench.methods.flight.roof_sweep import HEIGHTS_M, RoofCurve, density_of, peak_of, sweep_roofs
-from lodbench.methods.flight.unmapped_buildings import missing_buildings
+from lodbench.methods.flight.unmapped_buildings import unmapped_buildings
 
 Floats = NDArray[np.float64]
 
@@ -199,9 +199,9 @@ def findings_of(
     and whether it is ``determined``; ``buildings``: id, metres ``higher_m`` against the map and all other
     buildings, ``sigma_m``, number of ``photos``, ``apart_deg`` between the directions they look from, and
     whether it is in ``doubt``; ``lost``: photos placed by the others alone, and ``reasons`` why, by name;
-    ``changes``: buildings that stand in the map only (``gone_buildings``) and places where the map lacks one
-    (``missing_buildings``), with ``photos`` and ``apart_deg``. Nothing in the map is contradicted by photos
-    that look from one side only, nor by less than masks and pixels of this flight are wrong about.
+    ``changes``: buildings that stand in the map only (``demolished_buildings``) and places where the map
+    lacks one (``unmapped_buildings``), with ``photos`` and ``apart_deg``. Nothing in the map is contradicted
+    by photos that look from one side only, nor by less than masks and pixels of this flight are wrong about.
     """
     state = aligned.state
     kept = [int(k) for k in np.flatnonzero(state.weights > 0)]
@@ -209,7 +209,7 @@ def findings_of(
     views = views_of(kept_queries, poses, float(state.lens[0]))
     pictures = open_pictures(kept_queries, poses, state.lens[:2])
     curves = sweep_roofs(pictures, city_map)
-    changes = [*gone_buildings(views, city_map), *missing_buildings(views, city_map, pictures)]
+    changes = [*demolished_buildings(views, city_map), *unmapped_buildings(views, city_map, pictures)]
     gone = {change["id"] for change in changes if change["kind"] == "demolished"}
     heights = building_heights(aligned, curves, city_map.scene, params)
     centers = np.array([pose.center for pose in poses]).reshape(-1, 3)

@@ -98,7 +98,7 @@ class EdgeEvidence(NamedTuple):
     points: int  # how many points of all photos were summed
     photos: int  # how many photos
 
-    def nats(self) -> Floats:
+    def log_likelihoods(self) -> Floats:
         """Returns (H,) how well each height explains the photos. Eq. (F22) of docs/methods/flight.md."""
         return np.asarray(_ALONE * math.sqrt(min(self.points, _MOST_POINTS)) * self.logs / self.points)
 

@@ -193,7 +193,7 @@ def _together(curve: RoofCurve | None, edges: EdgeEvidence | None) -> RoofCurve 
     if edges is None:
         return curve
     colours = RoofCurve(np.zeros(len(edges.logs)), 0) if curve is None else curve
-    return RoofCurve(colours.nats + edges.nats(), max(colours.photos, edges.photos))
+    return RoofCurve(colours.nats + edges.log_likelihoods(), max(colours.photos, edges.photos))
 
 
 def _edge_evidence(

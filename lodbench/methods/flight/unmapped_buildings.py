@@ -45,7 +45,7 @@ _WIDE_M2 = 100.0
 _WITHIN_M = np.array([(0.5, 0.5), (0.5, 1.5), (1.5, 0.5), (1.5, 1.5)])
 
 
-def missing_buildings(
+def unmapped_buildings(
     views: Sequence[View], city_map: CityMap, pictures: Sequence[SweepPicture] = ()
 ) -> list[dict[str, Any]]:
     """Returns places where something stands that masks hold and the map has not, the largest first.
@@ -247,7 +247,7 @@ def _height(
     pictures: Sequence[SweepPicture],
     city_map: CityMap,
 ) -> dict[str, float | None] | None:
-    """Returns how high cells are, as ``missing_buildings`` has it; None where pixels show the ground there.
+    """Returns how high cells are, as ``unmapped_buildings`` has it; None where pixels show the ground there.
 
     Masks bound a height alone: near the nadir what they leave free is a cone over the place. None too where
     pixels do not determine it, and the place is so small that masks do not show whether it rises.

@@ -26,7 +26,7 @@ from lodbench.methods.region.answer import BLURS_PX, Answer, PoseFinalizer
 from lodbench.methods.region.line_likelihood import line_starts
 from lodbench.methods.region.params import RegionParams
 from lodbench.methods.region.roofs import RaisedRoofs
-from lodbench.methods.region.trust import SIGNS_STAGE, ConfidenceFeatures, success_probability
+from lodbench.methods.region.trust import CONFIDENCE_STAGE, ConfidenceFeatures, success_probability
 
 Floats = NDArray[np.float64]
 
@@ -139,7 +139,7 @@ def _search(
         trace={
             "coarse": (best_fit,),
             "evidence [nats]": tuple(logs[ranked]),
-            SIGNS_STAGE: tuple(features),
+            CONFIDENCE_STAGE: tuple(features),
         },
         covariance=answer.covariance,
         probability=mode_probability * success_probability(features),

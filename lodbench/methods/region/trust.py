@@ -27,7 +27,7 @@ _WEIGHT_SHARPNESS, _WEIGHT_BEYOND_HALF_WIDTHS = 7.06, 44.39
 
 
 # The trace of an answer stores its features under this key, which runs hold.
-SIGNS_STAGE = "signs [as of trust_of]"
+CONFIDENCE_STAGE = "signs [as of trust_of]"
 # Beyond these, ``contradictions`` names a feature: distance in metres, log-ratio in nats, sharpness.
 _FAR_APART_M, _FEW_LINE_NATS, _LOW_SHARPNESS = 2.0, 50.0, 0.2
 

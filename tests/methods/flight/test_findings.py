@@ -14,14 +14,14 @@ from lodbench.geometry.pose import vector_from_pose
 from lodbench.methods.flight import findings as module
 from lodbench.methods.flight.demolished_buildings import (
     apart_deg,
-    gone_buildings,
+    demolished_buildings,
     views_of,
     without_contradicted,
 )
 from lodbench.methods.flight.findings import BuildingHeight, _Outlines, _sigmas_of_doubt, building_heights
 from lodbench.methods.flight.params import FlightParams
 from lodbench.methods.flight.roof_sweep import HEIGHTS_M, RoofCurve
-from lodbench.methods.flight.unmapped_buildings import _grid, _shares, missing_buildings
+from lodbench.methods.flight.unmapped_buildings import _grid, _shares, unmapped_buildings
 from lodbench.synthesis.camera_paths import FLIGHT_PATHS
 from lodbench.synthesis.flights import MapErrors, change_map
 from lodbench.synthesis.mask_degradation import degrade_mask
@@ -126,14 +126,14 @@ def views(world, count=10):
 
 def test_a_right_map_lacks_nothing_and_has_nothing_too_much(world):
     city_map = CityMap(world, threads=1)
-    assert gone_buildings(views(world), city_map) == []
-    assert missing_buildings(views(world), city_map) == []
+    assert demolished_buildings(views(world), city_map) == []
+    assert unmapped_buildings(views(world), city_map) == []
 
 
 @pytest.mark.parametrize("seed", range(3))
 def test_a_building_too_many_is_gone_with_the_photos_that_should_show_it(world, seed):
     wrong, changed = change_map(world, MapErrors(extra=0.1), np.random.default_rng(seed))
-    found = gone_buildings(views(world), CityMap(wrong, threads=1))
+    found = demolished_buildings(views(world), CityMap(wrong, threads=1))
     assert [change["id"] for change in found] == changed["extra"]
     assert all(len(change["photos"]) >= 3 and change["probability"] > 0.9 for change in found)
 
@@ -141,7 +141,7 @@ def test_a_building_too_many_is_gone_with_the_photos_that_should_show_it(world, 
 @pytest.mark.parametrize("seed", range(3))
 def test_a_building_that_the_map_lacks_is_found_where_it_stands(world, seed):
     wrong, changed = change_map(world, MapErrors(missing=0.1), np.random.default_rng(seed))
-    found = missing_buildings(views(world), CityMap(wrong, threads=1))
+    found = unmapped_buildings(views(world), CityMap(wrong, threads=1))
     rows = [world.building_ids.index(name) for name in changed["missing"]]
     points = [world.vertices[world.vertex_starts[r] : world.vertex_starts[r + 1], :2] for r in rows]
     assert len(found) == len(rows)
@@ -158,9 +158,9 @@ def test_a_building_that_the_map_lacks_is_found_where_it_stands(world, seed):
 def test_it_does_not_matter_in_which_squares_the_ground_is_looked_at(world, monkeypatch):
     wrong, _ = change_map(world, MapErrors(missing=0.1), np.random.default_rng(1))
     shown, there = views(world, 6), CityMap(wrong, threads=1)
-    whole = missing_buildings(shown, there)
+    whole = unmapped_buildings(shown, there)
     monkeypatch.setattr("lodbench.methods.flight.unmapped_buildings._SQUARE", 5)
-    in_squares = missing_buildings(shown, there)
+    in_squares = unmapped_buildings(shown, there)
     assert len(whole) > 0
     assert [change["outline"] for change in in_squares] == [change["outline"] for change in whole]
     assert [change["share"] for change in in_squares] == pytest.approx([c["share"] for c in whole])
@@ -176,17 +176,17 @@ def test_a_photo_far_away_costs_no_more_than_another(world, monkeypatch):
         return _shares(places, *rest)
 
     monkeypatch.setattr("lodbench.methods.flight.unmapped_buildings._shares", noting)
-    found = missing_buildings([*shown, far], there)
+    found = unmapped_buildings([*shown, far], there)
     # The ground between them is twelve million squares.
     assert len(looked) < 60
-    assert len(found) == len(missing_buildings(shown, there)) > 0
+    assert len(found) == len(unmapped_buildings(shown, there)) > 0
 
 
 def test_two_photos_are_too_few(world):
     wrong, _ = change_map(world, MapErrors(missing=0.1, extra=0.1), np.random.default_rng(0))
     few = views(world)[:2]
-    assert gone_buildings(few, CityMap(wrong, threads=1)) == []
-    assert missing_buildings(few, CityMap(wrong, threads=1)) == []
+    assert demolished_buildings(few, CityMap(wrong, threads=1)) == []
+    assert unmapped_buildings(few, CityMap(wrong, threads=1)) == []
 
 
 def test_a_camera_below_the_city_s_usual_ground_sees_no_ground_kilometres_behind_it(world):
@@ -202,7 +202,7 @@ def test_a_camera_below_the_city_s_usual_ground_sees_no_ground_kilometres_behind
 def test_one_place_from_which_no_ground_is_seen_is_no_error(world):
     one = views(world, 4)[0]
     low = replace(one, pose=Pose.from_euler(EulerAngles(0.0, 0.0, 0.0), (0.0, 0.0, -500.0)))
-    assert missing_buildings([low] * 3, CityMap(world, threads=1)) == []
+    assert unmapped_buildings([low] * 3, CityMap(world, threads=1)) == []
 
 
 def test_a_court_that_masks_hold_lies_flat_and_is_no_building(world):
@@ -220,7 +220,7 @@ def test_a_court_that_masks_hold_lies_flat_and_is_no_building(world):
             canvas = mask.astype(np.uint8)
             cv2.fillConvexPoly(canvas, hull, 1)
             shown.append(replace(view, mask=canvas > 0))
-        found.append(missing_buildings(shown, there))
+        found.append(unmapped_buildings(shown, there))
     flat, standing = found
     assert flat == []
     (building,) = standing

@@ -14,7 +14,7 @@ from lodbench.methods.flight.demolished_buildings import views_of
 from lodbench.methods.flight.findings import _common
 from lodbench.methods.flight.roof_edges import SweepPicture, edge_evidence, open_pictures
 from lodbench.methods.flight.roof_sweep import HEIGHTS_M, RoofCurve, edge_points, roof_points, sweep_roofs
-from lodbench.methods.flight.unmapped_buildings import missing_buildings
+from lodbench.methods.flight.unmapped_buildings import unmapped_buildings
 from lodbench.synthesis.camera_paths import FLIGHT_PATHS
 from lodbench.synthesis.flights import MapErrors, change_map
 from tests.town import CAMERA, box_obj
@@ -70,7 +70,7 @@ def test_a_roof_of_one_colour_is_found_where_photos_have_its_edges(higher_m):
     found = edge_evidence(pictures, near, edges, is_seen, EDGE_HEIGHTS_M)
     assert list(found) == [7]
     assert (found[7].photos, found[7].points) == (2, 2 * len(edges[7]))
-    nats = found[7].nats()
+    nats = found[7].log_likelihoods()
     assert EDGE_HEIGHTS_M[np.argmax(nats)] == pytest.approx(higher_m, abs=0.3)
     assert nats.max() - np.median(nats) > 2.0
 
@@ -220,7 +220,7 @@ def test_what_the_map_lacks_has_a_height_with_a_sigma_or_none(world, photos):
         wrong, changed = change_map(world, MapErrors(missing=0.1), np.random.default_rng(seed))
         truth = [_base_and_rise(world, world.building_ids.index(name)) for name in changed["missing"]]
         there = CityMap(wrong, threads=1)
-        for place in missing_buildings(views_of(queries, poses, 0.0), there, pictures):
+        for place in unmapped_buildings(views_of(queries, poses, 0.0), there, pictures):
             middle = np.array(place["outline"][0]).mean(axis=0) - world.origin[:2]
             heights[seed, min(truth, key=lambda each: np.linalg.norm(each[0] - middle))[1]] = place
     assert len(heights) >= 2
@@ -249,9 +249,9 @@ def test_what_is_painted_on_the_ground_is_nothing_that_the_map_lacks(world, phot
         asked.append(points)
         return RoofCurve(np.where(heights_m < 0.6, 20.0, 0.0), len(pictures))
 
-    assert missing_buildings(shown, there, pictures)
+    assert unmapped_buildings(shown, there, pictures)
     monkeypatch.setattr("lodbench.methods.flight.unmapped_buildings.sweep_place", painted)
-    assert missing_buildings(shown, there, pictures) == []
+    assert unmapped_buildings(shown, there, pictures) == []
     assert asked
 
 
